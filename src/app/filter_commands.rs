@@ -351,7 +351,7 @@ impl App {
                 let id = if self.shown_buses().has_fixed_id(&frame) { frame.id } else { key.id };
                 Some(match key.kind {
                     super::IdentifierKind::Error => "type:err".to_owned(),
-                    _ => format!("id:{id}"),
+                    _ => format!("id:={id}"),
                 })
             }
             Page::Timeline => {

@@ -417,8 +417,8 @@ impl App {
         };
         let term = match key.kind {
             IdentifierKind::Error => "type:err".to_owned(),
-            IdentifierKind::Remote => format!("id:{} type:rtr", key.id),
-            IdentifierKind::Data => format!("id:{}", key.id),
+            IdentifierKind::Remote => format!("id:={} type:rtr", key.id),
+            IdentifierKind::Data => format!("id:={}", key.id),
         };
         self.show_frames_with(key.bus, &term);
     }

@@ -317,9 +317,9 @@ fn filter_keeps_the_selected_row_or_the_nearest() {
     assert_eq!(stage.app.view().traffic, Some(960));
     assert!(stage.screen().contains("/id:123  900 hidden"), "{}", stage.screen());
     stage.keys("Esc = ");
-    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "id:123");
+    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "id:=123");
     stage.keys("Esc !");
-    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "!id:123");
+    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "!id:=123");
     assert_eq!(stage.app.hidden_frames(), Some(100));
 }
 

@@ -261,6 +261,36 @@ fn two_devices_of_one_address_are_two_rows() {
     assert_eq!(row.device.name.as_deref(), Some("SPARE"));
 }
 
+/// As on the screen of the gateway itself.
+#[test]
+fn findings_of_a_conflict_at_one_address_are_one_problem() {
+    let mut stage = FleetStage::fleet(120, 40);
+    let finding = |kind: &str, confidence: &str, address: u8| {
+        json!({
+            "kind": kind, "confidence": confidence, "bus": "can0", "address": address,
+            "addresses": [address], "names": ["ACT"], "uids": ["OTHER"],
+            "text": format!("{kind} at {address}."), "remedy": "",
+        })
+    };
+    for (id, kind, confidence, address) in [
+        ("a", "one-address-two-identities", "suspected", 14),
+        ("b", "one-address-two-identities", "confirmed", 15),
+        ("c", "services-differ", "confirmed", 14),
+    ] {
+        stage.send(&format!("north/finding/can0/{id}"), &finding(kind, confidence, address));
+    }
+    assert_eq!(stage.keys("3").names(), "north:c14 north:b north:c");
+    let screen = stage.screen();
+    assert!(screen.contains("3 Problems 3 "), "{screen}");
+    assert!(!screen.contains("? 1"), "the suspected one is of the same conflict: {screen}");
+    let what = ["ACT at address 14.", "one-address-two-identities at 14."];
+    assert!(what.iter().all(|text| screen.contains(text)), "{screen}");
+    // Each of its findings is found.
+    assert_eq!(stage.filter("kind:two-identities").names(), "north:c14 north:b");
+    assert_eq!(stage.filter("uid:OTHER text:\"two-identities at 14\"").names(), "north:c14");
+    assert_eq!(stage.filter("is:suspected").names(), "");
+}
+
 #[test]
 fn file_that_a_gateway_cannot_use_is_named() {
     let mut stage = FleetStage::fleet(80, 24);

@@ -271,7 +271,7 @@ fields! {
     ["type" "kind"] Type "frame: req, rsp, data, dbg, err, std, rtr, or the beginning of a message type: type:rsp_cu; problem, event: part of the kind: kind:uid";
     ["mode"] Mode "mode of a device, in a heartbeat, in an event, by its beginning: mode:ufunc";
     ["uid"] Uid "part of a UID: of a device, in a heartbeat, of a problem";
-    ["id"] Id "digits in the identifier, ? is any: id:0201, id:071?0001; id:0x100..0x1FF";
+    ["id"] Id "digits in the identifier, ? is any: id:0201, id:071?0001; id:=123 all of them; id:0x100..0x1FF";
     ["len"] Length "bytes of data: len:8, len:>4, len:0..3";
     ["data"] Data "bytes in the data or in the transfer, ? is any digit, ^ the beginning, $ the end: data:\"01 ?? 0F\"";
     ["dt"] Interval "time since the frame before with the same identifier: dt:>50ms, dt:10ms..20ms";

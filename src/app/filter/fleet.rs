@@ -109,19 +109,26 @@ impl Filter {
         })
     }
 
-    /// Returns true if a finding matches, as a gateway published it.
+    /// Returns true if a problem matches, as a gateway published its findings: each test for one of them.
     pub fn matches_finding(&self, problem: &FleetProblem) -> bool {
-        let finding = &problem.finding;
+        let confidence = &problem.finding.confidence;
         let at = |value: &TextValue| problem.addresses().any(|it| value.is_address(it));
-        let named = |value: &TextValue| finding.names.iter().any(|it| value.is_in(it));
-        let uid = |value: &TextValue| finding.uids.iter().any(|it| value.is_in(it));
-        let kind =
-            |value: &TextValue| value.is_in(&finding.kind) || value.is_in(problem.headline());
+        let named = |value: &TextValue| {
+            problem.findings().flat_map(|it| &it.names).any(|it| value.is_in(it))
+        };
+        let uid = |value: &TextValue| {
+            problem.findings().flat_map(|it| &it.uids).any(|it| value.is_in(it))
+        };
+        let text = |value: &TextValue| problem.findings().any(|it| value.is_in(&it.text));
+        let kind = |value: &TextValue| {
+            problem.findings().any(|it| value.is_in(&it.kind))
+                || problem.headlines().any(|it| value.is_in(it))
+        };
         self.is_match(|test| match test {
             Test::Word(word) => {
                 word.is_in(problem.gateway.as_str())
                     || kind(word)
-                    || finding.confidence == word.text
+                    || *confidence == word.text
                     || named(word)
                     || at(word)
                     || uid(word)
@@ -131,8 +138,8 @@ impl Filter {
                 Field::Name => named(value),
                 Field::Device => named(value) || at(value),
                 Field::Type => kind(value),
-                Field::Text => value.is_in(&finding.text),
-                Field::State => value.begins(&finding.confidence),
+                Field::Text => text(value),
+                Field::State => value.begins(confidence),
                 Field::Bus => value.is_in(&problem.bus),
                 Field::Uid => uid(value),
                 _ => false,

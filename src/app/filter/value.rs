@@ -85,7 +85,7 @@ impl NumberRange {
     }
 }
 
-/// Digits of an identifier, anywhere in it, or a range of identifiers.
+/// Digits of an identifier, anywhere in it or all of them, or a range of identifiers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum IdPattern {
     Digits {
@@ -93,18 +93,20 @@ pub(super) enum IdPattern {
         mask: u32,
         value: u32,
         count: usize,
+        /// They are all digits.
+        is_whole: bool,
     },
     Range(NumberRange),
 }
 
 impl IdPattern {
-    /// Parses `0201`, `071?0001`, `0x100..0x1FF`, `>0x100`.
+    /// Parses `0201`, `071?0001`, `=123`, `0x100..0x1FF`, `>0x100`.
     pub fn parse(text: &str) -> Option<Self> {
-        let is_range = text.contains("..") || text.starts_with(['<', '>', '=']);
-        if is_range {
+        let whole = text.strip_prefix('=').filter(|digits| !digits.starts_with("0x"));
+        if text.contains("..") || text.starts_with(['<', '>', '=']) && whole.is_none() {
             return NumberRange::parse(text).map(Self::Range);
         }
-        let digits = text.strip_prefix("0x").unwrap_or(text);
+        let digits = text.strip_prefix("0x").or(whole).unwrap_or(text);
         let digit = |c: char| match c {
             '?' => Some(None),
             _ => c.to_digit(16).map(Some),
@@ -116,14 +118,19 @@ impl IdPattern {
             mask = mask << 4 | digit.map_or(0, |_| 0xF);
             value = value << 4 | digit.unwrap_or(0);
         }
-        (1..=8).contains(&count).then_some(Self::Digits { mask, value, count })
+        let is_whole = whole.is_some();
+        let is_possible = if is_whole { matches!(count, 3 | 8) } else { (1..=8).contains(&count) };
+        is_possible.then_some(Self::Digits { mask, value, count, is_whole })
     }
 
     /// Returns true if an identifier of so many digits matches.
     pub fn is_match(&self, id: u32, digits: usize) -> bool {
         match self {
             Self::Range(range) => range.contains(u64::from(id)),
-            Self::Digits { mask, value, count } => digits
+            Self::Digits { mask, value, count, is_whole: true } => {
+                digits == *count && id & mask == *value
+            }
+            Self::Digits { mask, value, count, is_whole: false } => digits
                 .checked_sub(*count)
                 .is_some_and(|last| (0..=last).any(|at| id >> (4 * at) & mask == *value)),
         }
@@ -291,7 +298,11 @@ mod tests {
         assert!(is_match("????????", 7));
         assert!(is_match("0x100..0x1ff", 0x1FF) && !is_match("0x100..0x1ff", 0x200));
         assert!(!IdPattern::parse("0001").unwrap().is_match(1, 3));
-        for text in ["", "x", "123456789", "0x", "1..x"] {
+        let is_whole = |id, digits| IdPattern::parse("=1?0").unwrap().is_match(id, digits);
+        assert!(is_whole(0x1F0, 3) && !is_whole(0x1F1, 3) && !is_whole(0x1F0, 8));
+        assert!(is_match("=02015402", 0x0201_5402) && !is_match("=02015402", 0x0201_5403));
+        assert!(is_match("=0x100", 0x100) && !is_match("=0x100", 0x101));
+        for text in ["", "x", "123456789", "0x", "1..x", "=", "=12", "=1234", "=12x"] {
             assert_eq!(IdPattern::parse(text), None, "{text}");
         }
     }

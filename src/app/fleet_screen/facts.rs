@@ -3,12 +3,13 @@
 //! Input: a gateway of [`crate::fleet::Fleet`]. Output: counts and texts, taken once for each change of
 //! the gateway. Does not know pages, filters or the selection.
 
-use crate::finding::{FindingKind, FindingState};
+use crate::finding::{FindingKind, FindingState, Grouping};
 use crate::fleet::{EventCounts, FleetGateway, GatewayName, GatewayState};
 use crate::inventory::{InventoryBus, InventoryDevice, InventoryFinding};
 use crate::status::BusState;
 use crate::time::Instant;
 use crate::wire::id::Address;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -23,11 +24,11 @@ pub struct GatewayFacts {
     pub present: usize,
     /// Lost devices.
     pub lost: usize,
-    /// Confirmed findings.
+    /// Confirmed problems.
     pub confirmed: usize,
     /// Confirmed conflicts among them.
     pub conflicts: usize,
-    /// Suspected findings.
+    /// Suspected problems.
     pub suspected: usize,
     /// Its buses.
     pub buses: Vec<InventoryBus>,
@@ -45,7 +46,7 @@ pub struct GatewayFacts {
     pub uids: BTreeSet<String>,
     /// Their modes.
     pub modes: BTreeSet<String>,
-    /// Its findings.
+    /// Its problems.
     pub problems: Vec<Arc<FleetProblem>>,
     /// Its des.json files that cannot be used, each with the error: `des.json: line 3, …`.
     pub file_errors: Vec<String>,
@@ -71,8 +72,8 @@ impl GatewayFacts {
             facts.file_errors = errors.map(|(path, error)| format!("{path}: {error}")).collect();
         }
         gateway.devices().filter(|device| !is_debug(device)).for_each(|it| facts.add_device(it));
-        for (bus, id, finding) in gateway.findings_by_id() {
-            facts.add_problem(FleetProblem::new(name, bus, id, finding));
+        for problem in problems_of(name, gateway) {
+            facts.add_problem(problem);
         }
         facts
     }
@@ -173,7 +174,29 @@ pub(super) fn is_debug(device: &InventoryDevice) -> bool {
     InventoryDevice::is_debug(device.address, device.name.as_deref(), device.uid.as_deref())
 }
 
-/// A finding of a gateway.
+/// Returns the problems of a gateway: its findings, of which those that an address conflict causes at one address
+/// are one problem, as on its own screen.
+fn problems_of(name: &GatewayName, gateway: &FleetGateway) -> Vec<FleetProblem> {
+    let mut problems = Vec::new();
+    let mut of_address = BTreeMap::<(String, u8), Vec<FleetProblem>>::new();
+    for (bus, id, finding) in gateway.findings_by_id() {
+        let problem = FleetProblem::new(name, bus, id, finding);
+        match finding.address.filter(|_| problem.is_of_address()) {
+            Some(address) => of_address.entry((bus.to_owned(), address)).or_default().push(problem),
+            None => problems.push(problem),
+        }
+    }
+    for mut all in of_address.into_values() {
+        all.sort_by_key(|it| (!it.is_confirmed(), Reverse(it.severity())));
+        let mut all = all.into_iter();
+        if let Some(head) = all.next() {
+            problems.push(FleetProblem { others: all.collect(), ..head });
+        }
+    }
+    problems
+}
+
+/// A problem of a gateway: a finding, and others with the same cause.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FleetProblem {
     /// The gateway.
@@ -185,13 +208,35 @@ pub struct FleetProblem {
     /// What was published.
     pub finding: InventoryFinding,
     kind: Option<FindingKind>,
+    /// Less certain or severe findings with the same cause, without others of their own.
+    others: Vec<FleetProblem>,
 }
 
 impl FleetProblem {
     fn new(gateway: &GatewayName, bus: &str, id: &str, finding: &InventoryFinding) -> Self {
         let kind = FindingKind::ALL.iter().find(|kind| kind.name() == finding.kind).copied();
         let (bus, id) = (bus.to_owned(), id.to_owned());
-        Self { gateway: gateway.clone(), bus, id, finding: finding.clone(), kind }
+        let (gateway, finding) = (gateway.clone(), finding.clone());
+        Self { gateway, bus, id, finding, kind, others: Vec::new() }
+    }
+
+    /// Returns true if it is one problem with others about its address.
+    fn is_of_address(&self) -> bool {
+        self.kind.is_some_and(|kind| kind.facts().grouping == Grouping::Address)
+    }
+
+    /// Its findings, the most certain and severe one first.
+    pub fn findings(&self) -> impl Iterator<Item = &InventoryFinding> {
+        self.all().map(|it| &it.finding)
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Self> {
+        std::iter::once(self).chain(&self.others)
+    }
+
+    /// The headlines of its findings.
+    pub fn headlines(&self) -> impl Iterator<Item = &str> {
+        self.all().map(Self::headline)
     }
 
     /// Returns true if the gateway is sure of it.
@@ -222,8 +267,12 @@ impl FleetProblem {
 
     /// Addresses that it is about.
     pub fn addresses(&self) -> impl Iterator<Item = Address> {
-        let own = self.finding.address.filter(|own| !self.finding.addresses.contains(own));
-        own.into_iter().chain(self.finding.addresses.iter().copied()).filter_map(Address::new)
+        let of_finding = |it: &InventoryFinding| {
+            let all = it.address.iter().chain(&it.addresses).copied();
+            all.filter_map(Address::new).fold(0_u128, |bits, at| bits | 1 << at.number())
+        };
+        let bits = self.findings().fold(0, |bits, finding| bits | of_finding(finding));
+        Address::all().filter(move |address| bits >> address.number() & 1 != 0)
     }
 }
 

@@ -114,9 +114,9 @@ pub struct FleetSums {
     pub lost: usize,
     /// Devices of other gateways, as they were last known.
     pub last_known: usize,
-    /// Confirmed findings.
+    /// Confirmed problems.
     pub confirmed: usize,
-    /// Suspected findings.
+    /// Suspected problems.
     pub suspected: usize,
 }
 

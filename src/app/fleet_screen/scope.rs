@@ -13,7 +13,7 @@ pub enum FleetPage {
     Main,
     /// Versions of services in use.
     Versions,
-    /// Findings.
+    /// Problems.
     Problems,
 }
 

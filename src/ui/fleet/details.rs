@@ -128,7 +128,10 @@ fn of_version(brush: &FleetBrush, row: &VersionRow) -> Vec<Line<'static>> {
 fn of_finding(brush: &FleetBrush, problem: &FleetProblem) -> Vec<Line<'static>> {
     let finding = &problem.finding;
     let (_, role) = of_problem(problem);
-    let mut lines = field(brush, "what", role, &finding.text);
+    let mut lines = Vec::new();
+    for finding in problem.findings() {
+        lines.extend(field(brush, "what", role, &finding.text));
+    }
     lines.extend(field(brush, "remedy", Role::New, &finding.remedy));
     if let Some(row) = brush.screen.gateway_row(&problem.gateway) {
         lines.extend(commands(brush, &row, Some(&problem.bus)));
@@ -173,7 +176,9 @@ fn of_device(brush: &FleetBrush, row: &FleetDevice) -> Vec<Line<'static>> {
             && problem.addresses().any(|it| it.number() == device.address);
         if is_here {
             let (_, role) = of_problem(problem);
-            lines.extend(field(brush, "problem", role, &problem.finding.text));
+            for finding in problem.findings() {
+                lines.extend(field(brush, "problem", role, &finding.text));
+            }
         }
     }
     lines.extend(commands(brush, &gateway, Some(&device.bus)));
