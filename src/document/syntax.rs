@@ -112,6 +112,7 @@ fn syntax_error(body: &str, error: &serde_json::Error) -> ParseError {
         _ if is_closing && after_comma => "trailing comma",
         _ if body[at..].starts_with('\'') => "JSON has double quotes only",
         "trailing characters" => "text after the end",
+        "expected ident" => "not a value: true, false and null are the only words",
         "invalid number" if is_padded => "a number must not begin with 0",
         message => message,
     };

@@ -435,7 +435,8 @@ fn draw_bar_list(
     let (lines, other_lines) = bar_lines(area, others.len());
     let mut since = if seconds > 0 { span_text(brush, seconds) } else { String::new() };
     if bars.len() > lines {
-        since = format!("{since}  {lines} of {}", bars.len());
+        // First: it stays where there is no room for both.
+        since = format!("{lines} of {}  {since}", bars.len());
     }
     heading(brush, Rect { height: 1, ..area }, title, &since);
     let below = Rect { y: area.y + 1, height: area.height - 1, ..area };

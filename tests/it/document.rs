@@ -159,6 +159,12 @@ fn invalid_json_is_rejected_with_its_position() {
             18,
         ),
         (b"[1 , ]", "line 1, column 6: trailing comma", "[1 , ]", 5),
+        (
+            b"[tru]",
+            "line 1, column 5: not a value: true, false and null are the only words",
+            "[tru]",
+            4,
+        ),
         (b"{\"a\":1,}", "line 1, column 8: trailing comma", "{\"a\":1,}", 7),
         (b"[1", "line 1, column 3: the file ends inside a list", "[1", 2),
         (b"{\"a\n\n", "line 1, column 4: unterminated string", "{\"a", 3),

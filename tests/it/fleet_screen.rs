@@ -648,10 +648,15 @@ fn escape_switches_the_filter_off_before_it_leaves_a_gateway() {
     stage.keys("Esc");
     assert!(stage.screen.opened().is_some());
     assert!(!stage.names().is_empty());
-    // The prompt uses the line that it shows.
+    // The prompt uses the line that it shows, and does not go on with one that is off.
+    let screen = stage.keys("/").screen();
+    assert!(!screen.contains("zzz") && !screen.contains("0 of"), "{screen}");
+    stage.keys("Esc \\");
+    let screen = stage.screen();
+    assert!(screen.contains("filter on: zzz"), "{screen}");
     let screen = stage.keys("/").screen();
     assert!(screen.contains("zzz") && screen.contains("0 of"), "{screen}");
-    stage.keys("Esc Esc");
+    stage.keys("Esc Esc Esc");
     assert!(stage.screen.opened().is_none());
 }
 

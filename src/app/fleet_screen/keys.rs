@@ -399,7 +399,8 @@ impl FleetScreen {
     fn ask_filter(&mut self) {
         let (text, is_on) = (self.filter().text.clone(), self.filter().is_on);
         self.scope_mut().has_details_alone = false;
-        let input = LineInput::new(text.clone());
+        // One that is switched off is not typed on.
+        let input = LineInput::new(if is_on { text.clone() } else { String::new() });
         let prompt = FleetPrompt { input, before: (text, is_on), ..Default::default() };
         self.overlay = FleetOverlay::Prompt(Box::new(prompt));
         self.use_typed_filter();

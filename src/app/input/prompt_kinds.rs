@@ -288,6 +288,14 @@ impl PromptLogic for AddressPrompt {
     fn validate(&self, text: &str, context: PromptContext) -> C {
         match self.check_address(text, context) {
             C::Rejected(why) => C::Rejected(why),
+            C::Warning(own) => match self.check_concurrent_change(text, context) {
+                // Both hold of an entry that is there; the second one says what Enter does.
+                Some(C::Warning(theirs)) if self.target.entry(context).is_some() => {
+                    let own = own.split_once("; Enter").map_or(&*own, |(own, _)| own);
+                    C::Warning(format!("{own}; {theirs}"))
+                }
+                theirs => theirs.unwrap_or(C::Warning(own)),
+            },
             check => self.check_concurrent_change(text, context).unwrap_or(check),
         }
     }

@@ -33,15 +33,18 @@ pub fn draw(brush: &mut DrawContext) {
     if matrix_start(app, width) > matrix_start(app, 0) {
         heading.push_span(brush.span(Role::Header, fit("UID", 9)));
     }
+    let hidden = table.names.len().saturating_sub(first + widths.len());
+    let hidden = hidden_text(hidden, first);
+    let end = width.saturating_sub(hidden.width());
     for (service, width) in services() {
-        heading.push_span(brush.span(Role::Header, fit(&service.to_string(), *width)));
-        heading.push_span(" ");
+        let room = end.saturating_sub(heading.width()).min(*width);
+        let name = fit(&service.to_string(), room);
+        heading.push_span(brush.span(Role::Header, fit(&name, width + 1)));
     }
     if table.names.is_empty() {
         heading.push_span(brush.span(Role::Muted, "no services are known yet"));
     }
-    let hidden = table.names.len().saturating_sub(first + widths.len());
-    draw_heading(brush, &heading, hidden, first);
+    draw_heading(brush, &heading, hidden);
     draw_editor_heading(brush, width);
     for (line, is_selected, row) in visible_rows(app, list.height) {
         let mut text = start(brush, row, is_selected, width);
@@ -72,19 +75,23 @@ fn draw_editor_heading(brush: &mut DrawContext, width: usize) {
     }
 }
 
-/// Draws the headings; at the right end the number of services that do not fit.
-fn draw_heading(brush: &mut DrawContext, heading: &Line, hidden: usize, first: usize) {
-    let header = brush.screen.header;
-    brush.line(header, 0, heading);
-    let text = match (first, hidden) {
-        (0, 0) => return,
+/// The numbers of services that do not fit, before the shown ones and behind them.
+fn hidden_text(hidden: usize, first: usize) -> String {
+    match (first, hidden) {
+        (0, 0) => String::new(),
         (first, 0) => format!(" ← {first}"),
         (0, hidden) => format!(" → {hidden}"),
         (first, hidden) => format!(" ← {first} → {hidden}"),
-    };
-    let width = (text.width() as u16).min(header.width);
+    }
+}
+
+/// Draws the headings; at the right end the numbers of services that do not fit.
+fn draw_heading(brush: &mut DrawContext, heading: &Line, hidden: String) {
+    let header = brush.screen.header;
+    brush.line(header, 0, heading);
+    let width = (hidden.width() as u16).min(header.width);
     let at = Rect { x: header.right() - width, width, ..header };
-    let line = Line::from(brush.span(Role::Title, text));
+    let line = Line::from(brush.span(Role::Title, hidden));
     brush.line(at, 0, &line);
 }
 

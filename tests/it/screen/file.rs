@@ -88,6 +88,10 @@ fn address_changed_on_disk_while_it_is_entered_is_told() {
     stage.until(24.0).keys("e Ctrl-u").text("55").write(&listed(77));
     let screen = stage.screen();
     assert!(screen.contains("address changed to 77 on disk; Enter overwrites it"), "{screen}");
+    // A device uses it, too.
+    let screen = stage.keys("Ctrl-u").text("30").screen();
+    let both = "30 is used by PSU; address changed to 77 on disk; Enter overwrites it";
+    assert!(screen.contains(both), "{screen}");
     // What is entered is what the file has now.
     let screen = stage.keys("Ctrl-u").text("77").screen();
     assert!(!screen.contains("overwrites"), "{screen}");
