@@ -194,8 +194,8 @@ impl App {
         redundancy: Redundancy,
     ) -> Option<String> {
         let place = |id: DeviceId| {
-            let (device, bus) = (self.buses.device(id)?, self.buses.get(id.bus)?);
-            Some(format!("{} @{}", bus.name, device.address))
+            let (device, bus) = (self.buses.device(id)?, self.buses.unique_name(id.bus));
+            Some(format!("{bus} @{}", device.address))
         };
         let (here, there) = (place(one)?, place(other)?);
         match redundancy {

@@ -29,7 +29,8 @@ pub(super) fn inventory_of<'a>(
     findings: impl Iterator<Item = &'a Finding>,
     has_path: bool,
 ) -> Inventory {
-    let names = unique_names(inputs.buses.as_slice());
+    let names = inputs.buses.indexed().map(|(index, _)| inputs.buses.unique_name(index));
+    let names: Vec<String> = names.collect();
     let name = |at: usize| names.get(at).cloned().unwrap_or_default();
     let buses = inputs.buses.iter().enumerate();
     let devices = buses.clone().flat_map(|(at, bus)| {
@@ -48,17 +49,6 @@ pub(super) fn inventory_of<'a>(
         is_file_known: has_path,
     }
     .normalized()
-}
-
-/// The names of the buses; one that another bus has already is followed by its number.
-fn unique_names(buses: &[Bus]) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for (at, bus) in buses.iter().enumerate() {
-        let name = crate::text::printable(bus.name.as_bytes());
-        let is_known = names.contains(&name);
-        names.push(if is_known { format!("{name} #{}", at + 1) } else { name });
-    }
-    names
 }
 
 fn bus_of(inputs: Inputs, name: String, bus: &Bus) -> InventoryBus {

@@ -284,6 +284,9 @@ pub fn end_of(text: &str, width: usize) -> String {
 /// Returns the name of a bus in at most `width` cells, different from the names of the other buses.
 pub fn bus_label(app: &App, bus: BusIndex, width: usize) -> String {
     let name = app.bus(bus).map_or("", Bus::name_without_rates);
+    if let Some(number) = app.shown_buses().number_of_equal(bus) {
+        return format!("{}{number}", short_name(name, width.saturating_sub(number.width())));
+    }
     let label = short_name(name, width);
     let others = app.buses().iter().map(Bus::name_without_rates).filter(|other| *other != name);
     let is_unique = others.into_iter().all(|other| short_name(other, width) != label);

@@ -139,6 +139,21 @@ impl Buses {
         Some((BusIndex(at as u8), &self.list[at]))
     }
 
+    /// Returns what tells a bus from an earlier one of the same name, as two logs of `can0` have: `#2`, its
+    /// number; `None` for any other bus.
+    pub fn number_of_equal(&self, index: BusIndex) -> Option<String> {
+        let (bus, before) = self.list.get(..=usize::from(index.0))?.split_last()?;
+        let is_equal = before.iter().any(|other| other.name == bus.name);
+        is_equal.then(|| format!("#{}", usize::from(index.0) + 1))
+    }
+
+    /// The name of a bus, printable, followed by its number if an earlier one has the same: `can0 #2`.
+    pub fn unique_name(&self, index: BusIndex) -> String {
+        let name = self.get(index).map_or("", |bus| &bus.name);
+        let name = crate::text::printable(name.as_bytes());
+        self.number_of_equal(index).map_or(name.clone(), |number| format!("{name} {number}"))
+    }
+
     /// Counter that changes when a finding of a bus is opened or has another state.
     pub fn findings_revision(&self) -> u64 {
         self.list.iter().map(|bus| 1 + bus.findings_revision()).sum()

@@ -296,7 +296,7 @@ impl PromptLogic for AddressPrompt {
                 }
                 theirs => theirs.unwrap_or(C::Warning(own)),
             },
-            check => self.check_concurrent_change(text, context).unwrap_or(check),
+            check @ C::Accepted(_) => self.check_concurrent_change(text, context).unwrap_or(check),
         }
     }
 

@@ -104,9 +104,9 @@ impl App {
     pub fn headline(&self, problem: &Problem) -> ProblemHeadline {
         let Words { label, short, long, full } = self.words_of(problem);
         let several = self.buses().len() > 1;
-        let bus = problem.bus().filter(|_| several).and_then(|bus| self.bus(bus));
+        let bus = problem.bus().filter(|_| several);
         let (on, of) = bus.map_or((String::new(), String::new()), |bus| {
-            let name = crate::text::printable(bus.name.as_bytes());
+            let name = self.shown_buses().unique_name(bus);
             (format!(" on {name}"), format!("{name} "))
         });
         match problem.key {

@@ -204,9 +204,9 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
             }
             _ => row.state.word().to_owned(),
         };
-        let bus = match row.bus.and_then(|bus| app.bus(bus)) {
+        let bus = match row.bus {
             Some(bus) if app.buses().len() > 1 && row.redundant_ids.is_empty() => {
-                format!(" on {}", bus.name)
+                format!(" on {}", app.shown_buses().unique_name(bus))
             }
             _ => String::new(),
         };

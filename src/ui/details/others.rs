@@ -118,22 +118,21 @@ impl DeviceDetails<'_, '_> {
         if !self.row.redundant_ids.is_empty() {
             self.add("", Role::Text, "redundant: the same services on each bus");
             for device in app.devices_of(self.row) {
-                let Some(bus) = app.bus(device.id.bus) else { continue };
+                let bus = app.shown_buses().unique_name(device.id.bus);
                 let since = format_time_of_day(app, device.presence_since);
                 let presence = device.presence;
                 let text = format!("@{} {presence} since {since}", device.address);
-                self.add(&bus.name, state_role(presence.into()), &text);
+                self.add(&bus, state_role(presence.into()), &text);
             }
         }
         for sibling in app.redundant_devices(device.id) {
-            let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
-                continue;
-            };
+            let Some(other) = app.device(sibling.id) else { continue };
+            let bus = app.shown_buses().unique_name(sibling.id.bus);
             if sibling.relation == Redundancy::Redundant {
                 continue;
             }
             let what = sibling.relation.words();
-            let text = format!("also on {} @{}, {what}", bus.name, other.address);
+            let text = format!("also on {bus} @{}, {what}", other.address);
             self.add("", Role::Text, &text);
         }
     }

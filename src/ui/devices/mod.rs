@@ -464,7 +464,9 @@ fn bus_range(names: &[String], width: usize) -> String {
     let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
     let mut text = first.clone();
     for other in others {
-        let short = other.strip_prefix(stem).filter(|rest| !rest.is_empty());
+        // Of a bus with the same name its number: `can0+#2`.
+        let number = other.strip_prefix(first.as_str()).filter(|rest| rest.starts_with('#'));
+        let short = number.or(other.strip_prefix(stem)).filter(|rest| !rest.is_empty());
         text = format!("{text}+{}", short.unwrap_or(other));
     }
     if text.width() > width && !others.is_empty() {

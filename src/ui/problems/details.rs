@@ -288,8 +288,9 @@ impl ProblemDetails<'_, '_> {
         let (app, problem) = (self.brush.app, &self.problem);
         let addresses: Vec<String> = problem.addresses().iter().map(ToString::to_string).collect();
         let names: Vec<String> = problem.names().iter().map(|it| it.quoted().to_string()).collect();
-        let bus = problem.bus().filter(|_| app.buses().len() > 1).and_then(|bus| app.bus(bus));
-        let buses: Vec<String> = bus.iter().map(|bus| bus.name.clone()).collect();
+        let bus = problem.bus().filter(|_| app.buses().len() > 1);
+        let buses: Vec<String> =
+            bus.into_iter().map(|bus| app.shown_buses().unique_name(bus)).collect();
         let mut seen = Vec::new();
         if problem.has_evidence() {
             let (first, last) =

@@ -123,6 +123,22 @@ fn equal_adapters_have_distinct_names() {
     }
 }
 
+/// As two logs of `can0`, or two socketcand hosts, have.
+#[test]
+fn buses_of_one_name_have_numbers() {
+    let mut pair = named_pair(["can0", "can0"]);
+    pair.run(0..20);
+    for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("3", 120)] {
+        let screen = pair.keys(page).screen(width, 40);
+        let rows = screen.lines().skip(4);
+        assert!(rows.clone().any(|row| row.contains("can0 ")), "{page}: {screen}");
+        assert!(rows.clone().any(|row| row.contains("can0#2")), "{page}: {screen}");
+    }
+    let inventory = pair.app.inventory();
+    let buses: Vec<&str> = inventory.buses.iter().map(|bus| bus.name.as_str()).collect();
+    assert_eq!(buses, ["can0", "can0 #2"]);
+}
+
 #[test]
 fn single_status_line_shows_the_failed_bus() {
     let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
