@@ -3,7 +3,7 @@
 //!
 //! Does not know how cells are computed.
 
-use super::brush::{DrawContext, bus_cell, fit};
+use super::brush::{DrawContext, bus_label, fit};
 use super::problems::boards::side_role;
 use crate::app::{Lane, LaneBoard, LaneCell, Lanes, clock_millis, format_step, format_time_of_day};
 use crate::discovery::Presence;
@@ -114,10 +114,10 @@ fn lane_line(brush: &DrawContext, lanes: &Lanes, lane: &Lane, is_selected: bool)
     let app = brush.app;
     let pointer = if is_selected { "▸" } else { " " };
     let mut spans = vec![brush.span(Role::Text, pointer)];
-    let mut width = usize::from(lanes.left) - 2;
-    if width > 20 {
-        spans.push(brush.span(Role::Muted, bus_cell(app, Some(lane.device.bus))));
-        width -= 7;
+    let (bus, width) = (usize::from(lanes.bus), usize::from(lanes.left - lanes.bus) - 2);
+    if bus > 0 {
+        let label = fit(&bus_label(app, lane.device.bus, bus - 1), bus - 1);
+        spans.push(brush.span(Role::Muted, format!("{label} ")));
     }
     let label = app.device(lane.device).map_or_else(String::new, |device| {
         let own = device.name.as_ref().map(|name| name.quoted().to_string());

@@ -634,7 +634,7 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
     parts
 }
 
-/// Returns which files are not there, beside others.
+/// Returns which files are not there, beside others: they give way first, unless one was there.
 fn absent_files(brush: &DrawContext, files: &[FileIndex]) -> Option<Part> {
     let text = match *files {
         [] => return None,
@@ -644,13 +644,19 @@ fn absent_files(brush: &DrawContext, files: &[FileIndex]) -> Option<Part> {
         }
         _ => format!("{} files not found", files.len()),
     };
-    Some(Part::new(WARNING, vec![brush.span(Role::Warning, text)]))
+    let (rank, role) = of_absent(brush, files, STATE);
+    Some(Part::new(rank, vec![brush.span(role, text)]))
 }
 
-/// Returns that none of the files is there; one that was there is missed.
-fn all_absent(brush: &DrawContext, files: &[FileIndex]) -> Part {
+/// Returns how files that are not there are shown: one that was there is missed.
+fn of_absent(brush: &DrawContext, files: &[FileIndex], rank: u8) -> (u8, Role) {
     let is_missed = files.iter().any(|file| brush.app.file_at(*file).has_valid_content());
-    let (rank, role) = if is_missed { (WARNING, Role::Warning) } else { (FILE, Role::Muted) };
+    if is_missed { (WARNING, Role::Warning) } else { (rank, Role::Muted) }
+}
+
+/// Returns that none of the files is there.
+fn all_absent(brush: &DrawContext, files: &[FileIndex]) -> Part {
+    let (rank, role) = of_absent(brush, files, FILE);
     let title = brush.span(Role::Title, format!("{} files ", files.len()));
     Part::new(rank, vec![title, brush.span(role, "not found")]).of_file()
 }

@@ -59,6 +59,24 @@ fn selected(app: &App, line: &str) -> Vec<u64> {
         .collect()
 }
 
+#[test]
+fn word_that_is_a_whole_identifier_selects_its_frames() {
+    let app = app_with(&frames_of_all_kinds());
+    let response = format!("{:08x}", id("RE", 14, 0, 2));
+    let heartbeats = format!("{:08X}", id("RBE", 14, 0, 1));
+    for (line, expected) in [
+        (response.as_str(), &[3][..]),
+        (&heartbeats, &[0]),
+        ("00000123", &[9]),
+        ("id:=123", &[8]),
+        // An address, and a part of an identifier.
+        ("123", &[]),
+        ("0000123", &[]),
+    ] {
+        assert_eq!(selected(&app, line), expected, "{line}");
+    }
+}
+
 /// One frame of each kind, a second apart.
 fn frames_of_all_kinds() -> Vec<Frame> {
     let uid = [0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x13];

@@ -109,6 +109,8 @@ struct WordTest {
     ends: Vec<NamedAddresses>,
     services: Vec<Services>,
     roles: Roles,
+    /// The word as a whole identifier; `None` for one that is none, or is an address.
+    id: Option<IdPattern>,
     text: TextValue,
 }
 
@@ -233,6 +235,9 @@ impl Lookup<'_> {
                 ends: self.named(|name, address| word.is_in(name) || word.is_address(address)),
                 services: self.services(|name, _| word.is_in(name)),
                 roles: roles(|role, kind| word.is_role(role, kind)),
+                id: Some(&word.text)
+                    .filter(|text| !Address::all().any(|it| it.to_string() == **text))
+                    .and_then(|text| IdPattern::parse(&format!("={text}"))),
                 text: word.clone(),
             })),
             Test::Text(field, values) => self.prepare_texts(*field, values),
@@ -499,6 +504,7 @@ impl TestedFrame<'_> {
             || self.is_destination_in(word.ends.get(bus))
             || self.is_service_in(word.services.get(bus))
             || word.roles.contains(self.role, self.header.map(Header::message_type))
+            || word.id.as_ref().is_some_and(|id| self.has_id(id))
             || {
                 let meaning = self.meaning();
                 !meaning.is_empty() && word.text.is_in(&meaning)

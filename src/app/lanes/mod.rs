@@ -31,8 +31,10 @@ const LONG_LABELS: u16 = 100;
 const LEFT: [u16; 2] = [10, 18];
 /// Columns behind the cells: the state at the shown moment.
 const RIGHT: [u16; 2] = [13, 14];
-/// Columns of the label of the bus, where there are several.
-const BUS_LABEL: u16 = 7;
+/// Columns of the label of the bus, where there are several; on a narrow screen none.
+const BUS_LABEL: [u16; 2] = [5, 7];
+/// Least width with such a label.
+const WITH_BUS: u16 = 60;
 /// Lengths of a cell to choose from, in milliseconds.
 const STEPS: [u64; 16] = [
     10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 30_000, 60_000, 120_000, 300_000,
@@ -65,8 +67,10 @@ pub struct Lanes {
     pub hidden: usize,
     /// Number of error frames of all buses in each cell.
     pub errors: Vec<u32>,
-    /// Cells of the label: with the pointer and a blank.
+    /// Cells of the label: with the pointer, the bus and a blank.
     pub left: u16,
+    /// Cells of the bus among them, with a blank; 0 without it.
+    pub bus: u16,
     /// Cells of the state at the right.
     pub right: u16,
 }
@@ -99,8 +103,14 @@ impl App {
     fn lane_columns(&self) -> (u16, u16) {
         let width = self.screen().lanes.width;
         let at = usize::from(width >= LONG_LABELS);
-        let bus = if self.buses().len() > 1 && at > 0 { BUS_LABEL } else { 0 };
-        (LEFT[at] + bus, RIGHT[at])
+        (LEFT[at] + self.lane_bus_columns(), RIGHT[at])
+    }
+
+    /// Columns of the label of the bus of a lane; 0 without one.
+    fn lane_bus_columns(&self) -> u16 {
+        let width = self.screen().lanes.width;
+        let is_shown = self.buses().len() > 1 && width >= WITH_BUS;
+        if is_shown { BUS_LABEL[usize::from(width >= LONG_LABELS)] } else { 0 }
     }
 
     /// The axis of the lanes: all that is kept, or at a zoom the time around the shown moment. It
@@ -180,7 +190,8 @@ impl App {
         let mut rows: Vec<Lane> = devices.into_iter().flat_map(lanes).collect();
         rows.truncate(height);
         let errors = self.errors_in_cells(&axis);
-        Lanes { axis, shown, rows, hidden, errors, left, right }
+        let bus = self.lane_bus_columns();
+        Lanes { axis, shown, rows, hidden, errors, left, bus, right }
     }
 
     /// Devices whose lanes are shown on so many lines, and the number of the others.

@@ -123,6 +123,22 @@ fn equal_adapters_have_distinct_names() {
     }
 }
 
+#[test]
+fn lanes_of_two_buses_name_their_bus() {
+    let scenarios = ["boiler", "drone"].map(|name| Scenario::builtin(name).unwrap());
+    let mut pair = Pair::new([&scenarios[0], &scenarios[1]]);
+    pair.run(0..20).keys("3 v");
+    for (width, labels) in [
+        (80, ["can0  10 FEED", "can1  10 IMU"]),
+        (120, ["can0    10 FEED", "can1    10 IMU"]),
+        (50, ["  10 FEED", "  10 IMU"]),
+    ] {
+        let screen = pair.screen(width, 40);
+        let rows = screen.lines().skip(3);
+        assert!(labels.iter().all(|label| rows.clone().any(|row| row.contains(label))), "{screen}");
+    }
+}
+
 /// As two logs of `can0`, or two socketcand hosts, have.
 #[test]
 fn buses_of_one_name_have_numbers() {
