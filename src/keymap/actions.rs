@@ -261,7 +261,7 @@ actions! {
     }
     Browse File: {
         EditAddress "edit-address" "Edit the static address in the row" "edit address" ["e"];
-        Add "add" "Add device to file" "add to file" ["a"];
+        Add "add" "Add device to file; of a listed one its services" "add to file" ["a"];
         AddAll "add-all" "Add all devices to file" "" ["A"];
         NewEntry "new-entry" "New entry: name and address" "new" ["n"];
         Rename "rename" "Rename the entry" "" ["R"];

@@ -617,6 +617,11 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
         }
         (A::Identifiers, ..) => view.traffic_view.next().title(),
         (A::Cancel, ..) => "back",
+        (A::Add, Page::Devices, _)
+            if brush.app.selected_row().is_some_and(|row| row.has_other_services) =>
+        {
+            "update file"
+        }
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,
     };
