@@ -155,11 +155,14 @@ const BUS_OFF: &str = "The controller is bus-off: too many transmit errors.";
 /// The same since it is on the bus again.
 const WAS_BUS_OFF: &str =
     "The controller was bus-off: too many transmit errors. It is on the bus again.";
+/// What helps against it then.
+const WAS_BUS_OFF_REMEDY: &str = "Check its bit rate and the wiring.";
 
-/// Changes the text of bus errors that are over: the controller is not bus-off any more.
+/// Changes text and remedy of bus errors that are over: the controller is not bus-off any more.
 pub(super) fn end_bus_off(finding: &mut Finding) {
     if finding.text == BUS_OFF {
         WAS_BUS_OFF.clone_into(&mut finding.text);
+        WAS_BUS_OFF_REMEDY.clone_into(&mut finding.remedy);
     }
 }
 
@@ -177,7 +180,7 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
         Cause::BusOff => {
             (BUS_OFF.to_owned(), "Check its bit rate and the wiring, then restart the interface.")
         }
-        Cause::WasBusOff => (WAS_BUS_OFF.to_owned(), "Check its bit rate and the wiring."),
+        Cause::WasBusOff => (WAS_BUS_OFF.to_owned(), WAS_BUS_OFF_REMEDY),
         Cause::NoAck => (
             format!("No ACK for descan's frames: {rate} failed attempts/s."),
             "Check the plug, that another device is on, and that the bit rate matches.",

@@ -4,12 +4,14 @@
 //! counters, and the last cause that still holds. Bounded: [`MAX_TOPICS`] topics, each by its first
 //! [`MAX_TOPIC_BYTES`] bytes, with a cause of [`MAX_CAUSE`] characters. Does not know what a document is.
 
-use super::topic::{GatewayName, TopicPath};
+use super::topic::{GatewayName, ROOT, TopicPath};
 use crate::text::{printable, shortened};
 use std::collections::BTreeMap;
 
 /// Number of topics that are remembered at most; further ones are counted alone.
 const MAX_TOPICS: usize = 1000;
+/// Number of topics of one gateway that are remembered at most, so that others have room.
+const MAX_GATEWAY_TOPICS: usize = 100;
 /// The first bytes of a topic by which it is remembered.
 const MAX_TOPIC_BYTES: usize = 1024;
 
@@ -41,6 +43,8 @@ pub struct FleetRejects {
     /// Messages of further topics since the last reading, and the last of them.
     beyond: u64,
     last_beyond: Option<RejectedTopic>,
+    /// One of them may be of a gateway of which no topic is remembered.
+    has_unknown_gateway: bool,
 }
 
 /// The last message of a topic was not used.
@@ -95,14 +99,19 @@ impl FleetRejects {
         self.topics.values().map(RejectedTopic::parts)
     }
 
-    /// Topic and cause of a document of that gateway that is not used; of one of any gateway if more are not
-    /// used than are remembered.
+    /// Topic and cause of a document of that gateway that is not used; of one of any gateway if more gateways have
+    /// such documents than are remembered.
     pub fn of_gateway(&self, gateway: &GatewayName) -> Option<&str> {
         let status = TopicPath::Status.of(gateway);
         let begin = status.trim_end_matches("status").as_bytes();
-        let known = self.topics.range(begin.to_vec()..).next();
-        let known = known.filter(|(topic, _)| topic.starts_with(begin)).map(|(_, it)| it);
-        known.or(self.last_beyond.as_ref()).map(|it| it.text.as_str())
+        let any = || self.last_beyond.as_ref().filter(|_| self.has_unknown_gateway);
+        self.topics_of(begin).next().or_else(any).map(|it| it.text.as_str())
+    }
+
+    /// Remembered topics that begin so.
+    fn topics_of(&self, begin: &[u8]) -> impl Iterator<Item = &RejectedTopic> {
+        let from = self.topics.range(begin.to_vec()..);
+        from.take_while(move |(topic, _)| topic.starts_with(begin)).map(|(_, rejected)| rejected)
     }
 
     /// Counts a message.
@@ -117,11 +126,15 @@ impl FleetRejects {
         let (topic_bytes, number) = (shown.len(), self.count());
         let rejected = RejectedTopic { text, topic_bytes, number, connection };
         let key = key_of(topic);
-        if self.topics.len() < MAX_TOPICS || self.topics.contains_key(key) {
+        let of_gateway =
+            gateway_part(key).map_or(0, |it| self.topics_of(it).take(MAX_GATEWAY_TOPICS).count());
+        let has_room = self.topics.len() < MAX_TOPICS && of_gateway < MAX_GATEWAY_TOPICS;
+        if has_room || self.topics.contains_key(key) {
             self.topics.insert(key.to_owned(), rejected);
         } else {
             self.beyond += 1;
             self.last_beyond = Some(rejected);
+            self.has_unknown_gateway |= of_gateway == 0 && gateway_part(key).is_some();
         }
     }
 
@@ -132,13 +145,20 @@ impl FleetRejects {
 
     /// A connection begins that brings all documents again.
     pub(super) fn begin_reading(&mut self) {
-        (self.beyond, self.last_beyond) = (0, None);
+        (self.beyond, self.last_beyond, self.has_unknown_gateway) = (0, None, false);
     }
 
     /// All that the broker has was received by this connection: other documents were cleared meanwhile.
     pub(super) fn retain(&mut self, connection: u32) {
         self.topics.retain(|_, topic| topic.connection == connection);
     }
+}
+
+/// The part of a topic that those of one gateway share: `descan/v1/GATEWAY/`.
+fn gateway_part(topic: &[u8]) -> Option<&[u8]> {
+    let name = topic.strip_prefix(ROOT.as_bytes())?.strip_prefix(b"/")?;
+    let end = name.iter().position(|&byte| byte == b'/')? + 1;
+    topic.get(..topic.len() - name.len() + end)
 }
 
 fn key_of(topic: &[u8]) -> &[u8] {

@@ -11,7 +11,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 /// First levels of all topics: the program and the version of the documents.
-const ROOT: &str = "descan/v1";
+pub(super) const ROOT: &str = "descan/v1";
 
 /// Longest topic that is read, in bytes.
 const MAX_TOPIC_BYTES: usize = 1024;

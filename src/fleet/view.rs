@@ -11,8 +11,8 @@ use crate::finding::FindingState;
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
 use crate::text::{on_one_line, printable, shortened};
 use crate::time::{Duration, Instant};
-use serde::Deserialize;
-use serde::de::IgnoredAny;
+use serde::de::{DeserializeOwned, IgnoredAny};
+use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Number of gateways at most; documents of further ones are counted and not used.
@@ -23,6 +23,9 @@ pub const MAX_DOCUMENT_BYTES: usize = 64 << 10;
 
 /// Number of buses, devices and findings of a gateway at most; further ones are counted and not used.
 pub const MAX_GATEWAY_DOCUMENTS: usize = 4096;
+
+/// Number of devices of one address that are used at most: boards that were there one after the other.
+const MAX_ADDRESS_DEVICES: usize = 64;
 
 /// Memory of all documents together, and of those of one gateway, at most, in bytes, as
 /// [`memory_of`] counts it.
@@ -93,11 +96,21 @@ pub struct GatewayStatus {
     #[serde(default)]
     pub events: Option<EventCounts>,
     /// Its des.json.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_default")]
     file: Option<GatewayFile>,
     /// Its des.json files, if its buses have several.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_default")]
     files: Vec<GatewayFile>,
+}
+
+/// Reads a value that only informs; one of another type is none.
+fn or_default<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: DeserializeOwned + Default,
+{
+    let value = serde_json::Value::deserialize(deserializer)?;
+    Ok(serde_json::from_value(value).unwrap_or_default())
 }
 
 impl GatewayStatus {
@@ -174,15 +187,15 @@ struct StoredDocument<T> {
     connection: u32,
 }
 
-/// The status of a gateway before its last will, as far as that does not have it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The status of a gateway before its last will.
+#[derive(Clone, Debug, PartialEq)]
 struct StatusBeforeWill {
     /// When the last will was received.
     will_at: Instant,
-    time: Option<f64>,
-    events: Option<EventCounts>,
+    content: GatewayStatus,
     received: Instant,
     is_received_late: bool,
+    is_silent: bool,
 }
 
 /// A gateway, and what it published.
@@ -296,9 +309,10 @@ impl FleetGateway {
         self.status.is_none() && self.count() == 0
     }
 
-    /// Number of documents besides the status.
+    /// Number of documents besides the status; each device of an address counts.
     fn count(&self) -> usize {
-        self.buses.len() + self.devices.len() + self.findings.len()
+        let devices: usize = self.devices.values().map(|it| it.content.len()).sum();
+        self.buses.len() + devices + self.findings.len()
     }
 
     /// Adds up the memory of all documents.
@@ -341,10 +355,9 @@ impl FleetGateway {
             return;
         };
         let Some(status) = &mut self.status else { return };
-        status.content.online = true;
-        status.content.reason.clear();
-        (status.content.time, status.content.events) = (before.time, before.events);
+        status.content = before.content;
         (self.received, self.is_received_late) = (before.received, before.is_received_late);
+        self.is_silent = before.is_silent;
     }
 
     /// Takes a document; returns the memory that it takes.
@@ -365,14 +378,18 @@ impl FleetGateway {
                     .map_err(|error| on_one_line(&error.to_string()))?;
                 bytes = memory_of(topic, payload, content.files.len());
                 let content = content.printable();
-                let before = self.status().filter(|before| before.online);
                 let is_will = !is_kept && !content.online && content.reason == "lost";
-                self.before_will = before.filter(|_| is_will).map(|before| StatusBeforeWill {
-                    will_at: now,
-                    time: before.time,
-                    events: before.events,
-                    received: self.received,
-                    is_received_late: self.is_received_late,
+                let before = self.status.as_ref().filter(|it| is_will && it.content.online);
+                self.before_will = before.map(|before| {
+                    // Both are there for a while.
+                    bytes += before.bytes;
+                    StatusBeforeWill {
+                        will_at: now,
+                        content: before.content.clone(),
+                        received: self.received,
+                        is_received_late: self.is_received_late,
+                        is_silent: self.is_silent,
+                    }
                 });
                 // After another connection the broker sends it again.
                 let is_again = (is_kept || !content.online) && self.status() == Some(&content);
@@ -394,7 +411,8 @@ impl FleetGateway {
             TopicPath::Device(bus, address) => {
                 let mut content =
                     InventoryDevice::parse_all(payload).map_err(|it| it.to_string())?;
-                let mut members = OTHER_DEVICE_MEMBERS * (content.len() - 1);
+                content.truncate(MAX_ADDRESS_DEVICES);
+                let mut members = OTHER_DEVICE_MEMBERS * content.len().saturating_sub(1);
                 for device in &mut content {
                     (device.bus, device.address) = (bus.clone(), address);
                     members += device.services.as_ref().map_or(0, Vec::len);

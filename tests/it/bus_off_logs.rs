@@ -280,13 +280,15 @@ fn bus_off_that_is_over_was_there() {
     log.beats(12, 1, 10.5, 60.0).write(folder);
     let found = events(folder);
     let of_bus = found.iter().filter(|event| event["finding"]["kind"] == "bus-errors");
-    let texts: Vec<(&str, &str)> = of_bus
+    let texts: Vec<(&str, &str, bool)> = of_bus
         .map(|event| {
             let part = |name: &str| event["finding"][name].as_str().unwrap();
-            (part("confidence"), part("text"))
+            (part("confidence"), part("text"), part("remedy").contains("restart"))
         })
         .collect();
-    let [.., ("confirmed", before), ("cleared", after)] = texts[..] else { panic!("{texts:?}") };
+    let [.., ("confirmed", before, true), ("cleared", after, false)] = texts[..] else {
+        panic!("{texts:?}")
+    };
     assert!(before.starts_with("The controller is bus-off"), "{texts:?}");
     assert!(after.starts_with("The controller was bus-off"), "{texts:?}");
 }

@@ -346,14 +346,18 @@ fn gateway_whose_documents_are_cleared_is_an_event() {
     }
     assert_eq!(stage.names(), "south north east");
     let screen = stage.screen();
-    assert!(screen.contains("all documents cleared"), "{screen}");
+    assert!(screen.contains("no documents any more"), "{screen}");
 }
 
 #[test]
 fn last_wills_of_a_broker_that_ends_lose_no_gateway() {
     for (since_will, expected) in [(0.5, "3 online  ○ 1 lost"), (3.0, "1 online  ○ 3 lost")] {
         let mut stage = FleetStage::fleet(80, 24);
-        stage.wait(2.0).screen();
+        let status = json!({
+            "online": true, "time": UNIX_START, "started_ms": 1,
+            "file": {"path": "des.json", "ok": false, "error": "line 3: a comma is missing"},
+        });
+        stage.send("west/status", &status).wait(2.0).screen();
         let will = json!({"online": false, "reason": "lost", "started_ms": 1, "descan": "0.1.0"});
         stage.send("north/status", &will).send("east/status", &will);
         stage.screen();
@@ -365,6 +369,8 @@ fn last_wills_of_a_broker_that_ends_lose_no_gateway() {
         let screen = stage.screen();
         assert!(screen.contains("AS OF"), "{screen}");
         assert!(screen.contains(expected), "{since_will}: {screen}");
+        let west = screen.lines().find(|line| line.contains(" west ")).unwrap();
+        assert!(west.contains('✗'), "its file is as it was: {screen}");
         // It is the state of then: another failure changes nothing, a connection does.
         stage.wait(1.0);
         let refused = "connection refused".to_owned();
@@ -829,6 +835,33 @@ fn documents_of_one_gateway_are_bounded() {
     assert!(stage.screen.rejects().last().unwrap().ends_with(": too many documents"));
     stage.status("big", 5.0).send("big/device/bus0/0", &json!({"address": 1, "name": "A"}));
     assert_eq!(stage.screen.rejects().oversized, 1, "known documents are replaced");
+}
+
+/// Each device of an address counts: a document of 128 kB could have thousands.
+#[test]
+fn devices_of_one_gateway_are_bounded() {
+    let mut stage = FleetStage::new(80, 24);
+    let others: Vec<Value> =
+        (0..500).map(|at| json!({"address": 1, "name": format!("N{at}")})).collect();
+    let document = json!({"address": 1, "name": "A", "others": others});
+    for bus in 0..100 {
+        stage.send(&format!("big/device/bus{bus}/1"), &document);
+    }
+    stage.status("big", 5.0).wait(3.0);
+    let devices = stage.filter("big").keys("Enter").names().split(' ').count();
+    assert!((4000..=MAX_GATEWAY_DOCUMENTS + 100).contains(&devices), "{devices}");
+    assert!(stage.screen.rejects().oversized > 0);
+}
+
+#[test]
+fn silent_gateway_stays_silent_when_the_broker_ends() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.wait(60.0).status("east", 5000.0).wait(20.0);
+    let will = json!({"online": false, "reason": "lost", "started_ms": 1, "descan": "0.1.0"});
+    stage.send("north/status", &will).wait(0.5);
+    assert_eq!(stage.filter("is:silent").names(), "west");
+    stage.screen.handle_failed(stage.now, "lost".to_owned(), Duration::from_secs(1));
+    assert_eq!(stage.names(), "north west");
 }
 
 #[test]

@@ -159,7 +159,7 @@ impl FleetEventLog {
 
     /// Takes that a gateway has no documents any more, at a Unix time by this machine.
     pub(super) fn note_removed(&mut self, gateway: GatewayName, time: f64) {
-        self.note_change(gateway, time, "all documents cleared", FleetEventKind::Other);
+        self.note_change(gateway, time, "no documents any more", FleetEventKind::Other);
     }
 
     fn note_change(&mut self, gateway: GatewayName, time: f64, text: &str, kind: FleetEventKind) {

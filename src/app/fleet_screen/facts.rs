@@ -350,13 +350,13 @@ impl FleetDevice {
         let of = |is_wanted: fn(&FleetProblem) -> bool| {
             problems.iter().any(|problem| is_wanted(problem) && at(problem))
         };
+        // One that left before is not part of it.
+        let is_part = place == 0 || device.is_present();
         Self {
             device: device.clone(),
             place,
-            // One that left before is not part of it.
-            is_in_conflict: (place == 0 || device.is_present())
-                && of(|it| it.is_confirmed() && it.is_conflict()),
-            is_suspected: of(|it| !it.is_confirmed() && it.is_conflict()),
+            is_in_conflict: is_part && of(|it| it.is_confirmed() && it.is_conflict()),
+            is_suspected: is_part && of(|it| !it.is_confirmed() && it.is_conflict()),
         }
     }
 }

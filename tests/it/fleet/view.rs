@@ -77,13 +77,36 @@ fn document_that_is_not_used_is_of_its_gateway() {
         fleet.handle_message(NOW, format!("descan/v1/{topic}").as_bytes(), b"", true);
         assert_eq!(of(&fleet, "b"), None, "cleared");
     }
-    // More than are remembered: it may be any one.
+    // However many one gateway has, of others nothing is doubtful.
     let mut fleet = Fleet::default();
-    for number in 0..1001 {
+    for number in 0..5000 {
         let topic = format!("descan/v1/evil/bus/{number}");
         fleet.handle_message(NOW, topic.as_bytes(), b"[]", true);
     }
+    fleet.handle_message(NOW, b"descan/v1/b/bus/can0", b"[]", true);
+    let rejects = fleet.rejects();
+    assert_eq!(rejects.of_gateway(&name("a")), None);
+    assert!(
+        rejects.of_gateway(&name("b")).is_some() && rejects.of_gateway(&name("evil")).is_some()
+    );
+    assert_eq!(rejects.open_count(), 5001);
+    // More gateways than are remembered: it may be any one.
+    for number in 0..1001 {
+        let topic = format!("descan/v1/evil{number}/bus/can0");
+        fleet.handle_message(NOW, topic.as_bytes(), b"[]", true);
+    }
     assert!(fleet.rejects().of_gateway(&name("a")).is_some());
+}
+
+/// Of other programs than descan.
+#[test]
+fn status_with_wrong_files_is_a_status() {
+    for files in [r#""file":"des.json""#, r#""files":null"#, r#""file":{"path":null,"ok":true}"#] {
+        let status = format!(r#"{{"online":true,"time":5,{files}}}"#);
+        let fleet = fleet(&[("a/status", &status)]);
+        let known = fleet.gateway(&name("a")).and_then(|gateway| gateway.status());
+        assert_eq!(known.map(|status| status.file_errors().count()), Some(0), "{files}");
+    }
 }
 
 #[test]
