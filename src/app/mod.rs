@@ -119,9 +119,9 @@ pub use capture::decoded::summary_of;
 pub use capture::{
     Call, CallCounts, CallKey, CallPart, CallResult, CallStats, Calls, CapturedHeartbeat,
     CapturedHeartbeats, CapturedLog, Decoded, FrameMeaning, FramePeriod, FrameRole,
-    FrameStatistics, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
-    InterleavedLogs, InterleavedOrder, Latency, NOTED_BYTES, StatisticsCount, StoredFrames,
-    Transfer, WrittenFrames,
+    FrameStatistics, FrameStore, IdentifierKey, IdentifierKind, IdentifierRows, IdentifierStats,
+    Identifiers, InterleavedLogs, InterleavedOrder, Latency, NOTED_BYTES, StatisticsCount,
+    StoredFrames, Transfer, WrittenFrames, add_identifier,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use composer_dialog::{ComposerDialog, DialogField, MAX_TEMPLATES};

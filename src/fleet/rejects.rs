@@ -99,8 +99,8 @@ impl FleetRejects {
         self.topics.values().map(RejectedTopic::parts)
     }
 
-    /// Topic and cause of a document of that gateway that is not used; of one of any gateway if more gateways have
-    /// such documents than are remembered.
+    /// Topic and cause of a document of that gateway that is not used; of one of any gateway if more gateways
+    /// have such documents than are remembered.
     pub fn of_gateway(&self, gateway: &GatewayName) -> Option<&str> {
         let status = TopicPath::Status.of(gateway);
         let begin = status.trim_end_matches("status").as_bytes();

@@ -1,6 +1,7 @@
 //! CSV logs: SavvyCAN's (GVRET), which is read and written, and python-can's, which is read.
 //!
-//! Known by their header lines; python-can's also by a row, as it writes no header where it appends. Does not know moments or bus numbers.
+//! Known by their header lines; python-can's also by a row, as it writes no header where it appends. Does
+//! not know moments or bus numbers.
 
 use super::channel::{ChannelNumbers, ONLY_BUS, bus_name};
 use super::dates::seconds;

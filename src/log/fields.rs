@@ -41,8 +41,8 @@ pub enum FieldFault {
     /// A value is missing, or another one than the column allows.
     #[error("a column is missing or has another value than the format allows")]
     Column,
-    /// A request to send a frame: no fault, but no frame of the bus.
-    #[error("a transmit request is no frame of the bus")]
+    /// A request to send a frame, which is counted: it was not on the bus.
+    #[error("a transmit request, which was not on the bus")]
     TransmitRequest,
     /// A type of entry that the format does not have.
     #[error("unknown type of entry")]

@@ -435,7 +435,7 @@ fn draw_bar_list(
     let (lines, other_lines) = bar_lines(area, others.len());
     let mut since = if seconds > 0 { span_text(brush, seconds) } else { String::new() };
     if bars.len() > lines {
-        // First: it stays where there is no room for both.
+        // The heading drops its last numbers first where it is too narrow.
         since = format!("{lines} of {}  {since}", bars.len());
     }
     heading(brush, Rect { height: 1, ..area }, title, &since);

@@ -4,7 +4,8 @@
 //! broadcasts have rows with their identifiers as they are, too: in another protocol no bits are random.
 //! For the same reason messages of DBC files have rows of their own, on a bus that speaks both.
 //!
-//! Bounded: three times 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
+//! Bounded: three times 4096 identifiers; the last 256 intervals of each, and those of the last minute as
+//! sums. A
 //! frame with a known identifier allocates nothing. Does not know how frames are shown.
 
 use super::decoded::FrameRole;

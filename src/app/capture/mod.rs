@@ -32,7 +32,7 @@ pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
 pub use interleaved_logs::{InterleavedLogs, InterleavedOrder};
-pub use statistics::{FrameStatistics, StatisticsCount};
+pub use statistics::{FrameStatistics, IdentifierRows, StatisticsCount, add_identifier};
 pub use transfer::Transfer;
 
 use super::buses::Buses;
@@ -44,7 +44,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Header, Service};
 use crate::wire::isotp::Pci;
 use filtered_frames::FilteredFrames;
-use statistics::{StatisticsHistory, add_identifier};
+use statistics::StatisticsHistory;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -101,7 +101,7 @@ impl Traffic {
             return;
         }
         let number = self.capture.end();
-        let link = add_identifier(&mut self.identifiers, frame, number, buses);
+        let link = add_identifier(&mut self.identifiers, frame, number, buses).link;
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
         }

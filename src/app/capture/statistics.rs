@@ -42,21 +42,31 @@ impl FrameStatistics {
     }
 }
 
-/// Counts a frame of these buses in the tables of identifiers; returns its row in the first one.
-pub(super) fn add_identifier(
+/// Places of the rows of a frame in the tables of identifiers; `None` where it has none.
+#[derive(Clone, Copy, Debug)]
+pub struct IdentifierRows {
+    /// In the first table, with the frame before.
+    pub link: Option<IdentifierLink>,
+    /// Among the identifiers as they are.
+    pub unmasked: Option<usize>,
+    /// Among the broadcasts where DBC files have messages.
+    pub described: Option<usize>,
+}
+
+/// Counts a frame of these buses in the tables of identifiers that are for it.
+pub fn add_identifier(
     identifiers: &mut Identifiers,
     frame: &Frame,
     number: u64,
     buses: &Buses,
-) -> Option<IdentifierLink> {
+) -> IdentifierRows {
     let link = identifiers.add(frame, number);
-    if !buses.speaks_des(frame.bus) {
-        identifiers.add_unmasked(frame, number);
-    }
-    if !buses.messages().is_empty() {
-        identifiers.add_described(frame, number, || buses.has_message(frame));
-    }
-    link
+    let is_unmasked = !buses.speaks_des(frame.bus);
+    let unmasked = is_unmasked.then(|| identifiers.add_unmasked(frame, number)).flatten();
+    let has_message = || buses.has_message(frame);
+    let is_described = !buses.messages().is_empty();
+    let described = is_described.then(|| identifiers.add_described(frame, number, has_message));
+    IdentifierRows { link, unmasked, described: described.flatten() }
 }
 
 /// Statistics at the end of a second.

@@ -174,8 +174,8 @@ pub(super) fn is_debug(device: &InventoryDevice) -> bool {
     InventoryDevice::is_debug(device.address, device.name.as_deref(), device.uid.as_deref())
 }
 
-/// Returns the problems of a gateway: its findings, of which those that an address conflict causes at one address
-/// are one problem, as on its own screen.
+/// Returns the problems of a gateway: its findings, of which those that an address conflict causes at one
+/// address are one problem, as on its own screen.
 fn problems_of(name: &GatewayName, gateway: &FleetGateway) -> Vec<FleetProblem> {
     let mut problems = Vec::new();
     let mut of_address = BTreeMap::<(String, u8), Vec<FleetProblem>>::new();

@@ -170,8 +170,9 @@ fn reading(text: &mut String, problem: &Problem) {
         text,
         "- An identifier has 29 bits: U, D, R, B, ERR (one bit each, from bit 28 on), SRC and DST \
          (7 bits each), SRV (10 bits). R=1 is a response, which with ERR=0 reports an error; B=1 is a \
-         broadcast, U=1 a sender that is not in a working mode. In a broadcast DST is a random number (CAN platform §4.1). U, D, R, B and ERR \
-         give the message type, here {} and the like (CAN platform §4.3).",
+         broadcast, U=1 a sender that is not in a working mode. In a broadcast DST is a random number \
+         (CAN platform §4.1). U, D, R, B and ERR give the message type, here {} and the like \
+         (CAN platform §4.3).",
         MessageType::RspCcTgt.name()
     );
     let has =

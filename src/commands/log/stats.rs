@@ -3,7 +3,9 @@
 //! Input: frames in the order of the log. Bounded by the tables of identifiers and calls. Does not know
 //! how they are printed.
 
-use crate::app::{App, CallStats, Calls, ErrorKinds, FrameRole, IdentifierStats, Identifiers};
+use crate::app::{
+    App, CallStats, Calls, ErrorKinds, FrameRole, IdentifierStats, Identifiers, add_identifier,
+};
 use crate::error_report::ErrorReport;
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
@@ -79,27 +81,23 @@ impl LogStats {
         if frame.kind == FrameKind::Error {
             self.errors.add(ErrorReport::of(frame));
         }
-        let link = self.identifiers.add(frame, self.frames);
-        if let Some(link) = link {
-            add_interval(&mut self.intervals, link.row, time);
-        }
-        if !app.history().speaks_des(frame.bus)
-            && let Some(row) = self.identifiers.add_unmasked(frame, self.frames)
-        {
-            add_interval(&mut self.unmasked_intervals, row, time);
-        }
-        let history = app.history();
-        if !history.messages().is_empty()
-            && let Some(row) =
-                self.identifiers.add_described(frame, self.frames, || history.has_message(frame))
-        {
-            add_interval(&mut self.described_intervals, row, time);
+        let rows = add_identifier(&mut self.identifiers, frame, self.frames, app.history());
+        let counted = [
+            (&mut self.intervals, rows.link.map(|link| link.row)),
+            (&mut self.unmasked_intervals, rows.unmasked),
+            (&mut self.described_intervals, rows.described),
+        ];
+        for (intervals, row) in counted {
+            if let Some(row) = row {
+                add_interval(intervals, row, time);
+            }
         }
         self.frames += 1;
     }
 
     /// Rows of identifiers, as they are on buses that speak another protocol and of messages of DBC files,
-    /// with the intervals in the whole log: `None` before the second frame, and for requests and responses, which have no period.
+    /// with the intervals in the whole log: `None` before the second frame, and for requests and responses,
+    /// which have no period.
     pub fn identifier_rows<'a>(
         &'a self,
         app: &'a App,
